@@ -10,7 +10,8 @@ moment. Times are given by the processor and by the clock, which includes the wa
 
 With `--laps`, a circle of 360 m is driven so often (300 frames each time), with a loop at 95 of 100 frames to any
 earlier lap. Printed are the times of each tenth of the drive and the size of the graph; the controls are three laps,
-and ten with a node of each pass.
+and ten with a node of each pass. Then the laps once more with loops to the first three alone, as a map has them that
+thins later ones, and with errors of odometry that each lap repeats: no random walk explains what they add up to.
 """
 
 import argparse
@@ -88,8 +89,11 @@ def make_drive(poses: Array, every: int, seed: int = 0) -> SyntheticDrive:
     return SyntheticDrive(poses, motions, tuple(loops), np.ones(len(loops), bool))
 
 
-def make_laps(laps: int, seed: int = 0) -> SyntheticDrive:
-    """Make a circle that is driven so often, with noisy, biased odometry and loops to any earlier lap."""
+def make_laps(laps: int, seed: int = 0, repeats_errors: bool = False) -> SyntheticDrive:
+    """Make a circle that is driven so often, with noisy, biased odometry and loops to any earlier lap.
+
+    With errors that each lap repeats, which are five times as large in rotation, loops join it to the first three laps.
+    """
     rng = np.random.default_rng(seed)
     angle, radius = 2 * np.pi / FRAMES_OF_A_LAP, LAP_M / (2 * np.pi)
     frames = np.arange(laps * FRAMES_OF_A_LAP)
@@ -97,13 +101,16 @@ def make_laps(laps: int, seed: int = 0) -> SyntheticDrive:
     poses[:, :3, :3] = Rotation.from_rotvec(np.outer(angle * frames, [0.0, 1.0, 0.0])).as_matrix()
     poses[:, 0, 3] = radius * (1.0 - np.cos(angle * frames))
     poses[:, 2, 3] = radius * np.sin(angle * frames)
-    motions = tuple(
-        se3.inverse(poses[k]) @ poses[k + 1] @ se3.exp(STEP_BIAS + rng.normal(0.0, STEP_SIGMAS)) for k in frames[:-1]
-    )
-    loops = []
+    errors = STEP_BIAS + rng.normal(0.0, STEP_SIGMAS, (len(frames), 6))
+    if repeats_errors:
+        errors = np.tile(errors[:FRAMES_OF_A_LAP] * np.repeat([5.0, 1.0], 3), (laps, 1))
+    motions = tuple(se3.inverse(poses[k]) @ poses[k + 1] @ se3.exp(errors[k]) for k in frames[:-1])
+    loops, last_lap = [], 3 if repeats_errors else laps
     for query in range(FRAMES_OF_A_LAP, len(poses)):
         if rng.random() < SHARE_WITH_LOOP:
-            match = query % FRAMES_OF_A_LAP + FRAMES_OF_A_LAP * int(rng.integers(query // FRAMES_OF_A_LAP))
+            match = query % FRAMES_OF_A_LAP + FRAMES_OF_A_LAP * int(
+                rng.integers(min(query // FRAMES_OF_A_LAP, last_lap))
+            )
             T = se3.inverse(poses[match]) @ poses[query] @ se3.exp(rng.normal(0.0, LOOP_SIGMAS))
             loops.append(LoopClosure(query, match, T, np.diag(LOOP_SIGMAS**2), 100))
     return SyntheticDrive(poses, motions, tuple(loops), np.ones(len(loops), bool))
@@ -200,12 +207,13 @@ def print_safety(poses: Array) -> None:
 def print_long_drive(laps: int) -> None:
     """Print the cost of a drive of laps by its tenths, and that of the controls."""
     every_pass = PoseGraphConfig(loop_selection=LoopSelectionConfig(known_places=KnownPlaceConfig(max_passes=10**9)))
-    for title, count, config in (
-        (f"{laps} laps", laps, None),
-        ("control: 3 laps", 3, None),
-        ("control: 10 laps, a node of each pass", 10, every_pass),
+    for title, count, repeats_errors, config in (
+        (f"{laps} laps", laps, False, None),
+        ("control: 3 laps", 3, False, None),
+        ("control: 10 laps, a node of each pass", 10, False, every_pass),
+        (f"{laps} laps with the same errors", laps, True, None),
     ):
-        drive = with_false_runs(make_laps(count), count, 1, 3.5, seed=0)
+        drive = with_false_runs(make_laps(count, 0, repeats_errors), count, 1, 3.5, seed=0)
         result = run_online(drive, config)
         tenths = np.array_split(result.processor_ms, 10)
         last = {event.loop: event.used for event in result.graph.loop_events}

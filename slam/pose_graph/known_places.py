@@ -141,9 +141,11 @@ class KnownPlaces:
         if run.last == self._nodes.num_attached - 1:
             self._nodes.detach(run.first)
             return
-        *made, after = self._nodes.insert_nodes(run.first, run.last)
+        made, after = self._nodes.insert_nodes(run.first, run.last)
         for node in made:
             self._add(node)
+        if after is None:
+            return
         before = after.previous
         self._graph.replace_motion(before.node, after.number, before.T_node_frame, before.covariance)
 

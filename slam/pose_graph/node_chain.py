@@ -134,25 +134,28 @@ class NodeChain:
         for frame in range(first, len(self)):
             reference = self._space(frame, reference)
 
-    def insert_nodes(self, first: int, last: int) -> list[NewNode]:
+    def insert_nodes(self, first: int, last: int) -> tuple[list[NewNode], NewNode | None]:
         """Replace the places of located frames by nodes of their own.
 
         Args:
             first: the first of the frames.
-            last: the last of them; a node has been made since.
+            last: the last of them; frames behind it have been attached since.
 
         Returns:
-            The new nodes, and the first node after them, which is now joined to the last of them.
+            The new nodes, and the first node behind them, which is now joined to the last of them. None where there is
+            no such node: where nothing behind them has become one yet, or was located in a known place again.
         """
         reference = int(self._references.rows[first - 1])
         after = last + 1
-        while self._references.rows[after] <= last:
+        while after < len(self) and self._references.rows[after] <= last:
             after += 1
         self._nodes.rows[first:after] = _UNKNOWN
         for frame in range(first, after):
             reference = self._space(frame, reference)
-        made = self._make_nodes(first, after)
-        return [*made, NewNode(int(self._nodes.rows[after]), self._follow(after - 1, after))]
+        made = self._make_nodes(first, min(after, self.num_attached))
+        if after >= self.num_attached or self._node_frames.rows[self._nodes.rows[after]] != after:
+            return made, None
+        return made, NewNode(int(self._nodes.rows[after]), self._follow(after - 1, after))
 
     def __getitem__(self, frame: int) -> NodeAttachment:
         if frame < self.num_attached:

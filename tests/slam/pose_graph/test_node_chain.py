@@ -106,7 +106,8 @@ def test_located_frames_can_be_given_back_to_odometry(is_past: bool) -> None:
     if is_past:
         for node in nodes.attach(80):
             T_world_nodes.append(T_world_nodes[node.previous.node] @ node.previous.T_node_frame)
-        *made, after = nodes.insert_nodes(41, 52)
+        made, after = nodes.insert_nodes(41, 52)
+        assert after is not None
         for node in made:
             T_world_nodes.append(T_world_nodes[node.previous.node] @ node.previous.T_node_frame)
         assert len(made) > 2
@@ -119,6 +120,25 @@ def test_located_frames_can_be_given_back_to_odometry(is_past: bool) -> None:
     else:
         nodes.detach(41)
     np.testing.assert_allclose(nodes.poses(np.array(T_world_nodes))[:53], chain.poses[:53], atol=1e-9)
+
+
+@pytest.mark.parametrize("is_located_again", [False, True])
+def test_located_frames_are_given_back_where_no_node_of_its_own_follows(is_located_again: bool) -> None:
+    nodes, chain = chained(laps(laps=1.0).motions, NodeSpacing(3.5, NO_TURN))
+    nodes.attach(40)
+    nodes.locate(3, np.tile(np.eye(4), (12, 1, 1)), np.eye(6))
+    T_world_nodes = list(chain.poses[nodes.node_frames])
+    assert nodes.attach(53) == []  # too near to the last located frame
+    if is_located_again:
+        nodes.locate(4, np.tile(np.eye(4), (6, 1, 1)), np.eye(6))
+    made, after = nodes.insert_nodes(41, 52)
+    assert after is None
+    for node in made:
+        T_world_nodes.append(T_world_nodes[node.previous.node] @ node.previous.T_node_frame)
+    poses = nodes.poses(np.array(T_world_nodes))
+    np.testing.assert_allclose(poses[:54], chain.poses[:54], atol=1e-9)
+    if is_located_again:
+        np.testing.assert_allclose(poses[54:60], np.tile(T_world_nodes[4], (6, 1, 1)), atol=1e-12)
 
 
 def test_a_frame_has_the_covariance_of_the_chain_from_its_node() -> None:
