@@ -245,10 +245,10 @@ class PoseGraph:
         last = self._last_used
         if gate.passed or last is None or not self._selector.is_used(last):
             return gate
-        again = self._compare(closure, self._way_through(self.config.with_noise_floor(self._loops[last]), closure))
+        again = self._compare(closure, self._motion_through(self.config.with_noise_floor(self._loops[last]), closure))
         return again if again.passed else gate
 
-    def _way_through(self, used: LoopClosure, closure: LoopClosure) -> RelativeMotion:
+    def _motion_through(self, used: LoopClosure, closure: LoopClosure) -> RelativeMotion:
         """From a loop's match to its query by odometry to the match of a loop in use, that loop, and odometry again."""
         before = self._chain.between(closure.match, used.match)
         after = self._chain.between(used.query, closure.query)

@@ -31,6 +31,13 @@ class Loops(NullViewer):
             self.corrected.append(view.query)
 
 
+class Frames(list[Frame]):
+    """Frames of a recording, as far as the viewer needs it."""
+
+    def read_left(self, index: int) -> np.ndarray:
+        return self[index].left
+
+
 def result(index: int, sideways_m: float, is_used: bool) -> FrameResult:
     """A frame that closes a loop; it stands beside where its motion of one metre would bring it."""
     pose = np.eye(4)
@@ -45,7 +52,7 @@ def result(index: int, sideways_m: float, is_used: bool) -> FrameResult:
 def shown(sideways_m: list[float], is_used: bool = True) -> list[int]:
     viewer, graph = Loops(), SimpleNamespace(poses=lambda: np.eye(4)[None])
     slam = SimpleNamespace(components=SimpleNamespace(graph=graph))
-    dataset = [Frame(index, 0.1 * index, IMAGE, IMAGE) for index in range(len(sideways_m))]
+    dataset = Frames(Frame(index, 0.1 * index, IMAGE, IMAGE) for index in range(len(sideways_m)))
     visualizer = RunVisualizer(slam, viewer, dataset, MatrixRecorder(10))
     for index, offset in enumerate(sideways_m):
         visualizer.show(result(index, offset, is_used))
