@@ -108,9 +108,8 @@ def make_laps(laps: int, seed: int = 0, repeats_errors: bool = False) -> Synthet
     loops, last_lap = [], 3 if repeats_errors else laps
     for query in range(FRAMES_OF_A_LAP, len(poses)):
         if rng.random() < SHARE_WITH_LOOP:
-            match = query % FRAMES_OF_A_LAP + FRAMES_OF_A_LAP * int(
-                rng.integers(min(query // FRAMES_OF_A_LAP, last_lap))
-            )
+            lap = int(rng.integers(min(query // FRAMES_OF_A_LAP, last_lap)))
+            match = query % FRAMES_OF_A_LAP + FRAMES_OF_A_LAP * lap
             T = se3.inverse(poses[match]) @ poses[query] @ se3.exp(rng.normal(0.0, LOOP_SIGMAS))
             loops.append(LoopClosure(query, match, T, np.diag(LOOP_SIGMAS**2), 100))
     return SyntheticDrive(poses, motions, tuple(loops), np.ones(len(loops), bool))

@@ -149,7 +149,7 @@ class OnlineLoopSelector:
         Args:
             number: number of the loop, in the order in which they are added.
             loop: the loop between frames, noise floor included.
-            gate: test of the loop against odometry alone.
+            gate: test of the loop against odometry.
         """
         reason = self._assess(number, loop) if gate.passed else gate.reason
         used = self.is_used(number)

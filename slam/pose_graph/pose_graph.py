@@ -238,8 +238,8 @@ class PoseGraph:
     def _gate(self, closure: LoopClosure) -> GateResult:
         """Test a loop against odometry since its match; if that drifts too far, since the last loop in use.
 
-        A constant error of odometry, which many laps add up, is explained by no drift that grows from one lap to the
-        next. But the map knows where the camera was a moment ago.
+        Errors of odometry that each lap repeats add up to more than the drift model explains. But the map knows where
+        the camera was a moment ago.
         """
         gate = self._compare(closure, self._chain.between(closure.match, closure.query))
         last = self._last_used
@@ -257,7 +257,7 @@ class PoseGraph:
         return RelativeMotion(
             T_match_used @ after.T_first_second,
             se3.compose_covariance(covariance, after.T_first_second, after.covariance),
-            abs(before.path_length_m) + abs(after.path_length_m),
+            before.path_length_m + after.path_length_m,
         )
 
     def _compare(self, closure: LoopClosure, between: RelativeMotion) -> GateResult:
