@@ -32,7 +32,7 @@ from slam.loop_closing.loop_closer import LoopClosure
 from slam.pipeline.provenance import peak_memory_mb
 from slam.pose_graph.optimization.edges import Edges, from_measurements
 from slam.pose_graph.optimization.gtsam_solver import chordal_initialization, optimize, refine
-from slam.pose_graph.optimization.planar_or_spatial import SE3, compose, inverse
+from slam.pose_graph.optimization.lie_groups import SE3, compose, inverse
 from slam.pose_graph.pose_graph import PoseGraph, PoseGraphConfig
 from slam.pose_graph.robust.backends import BACK_ENDS, DEFAULT, LoopProblem, solve
 from slam.pose_graph.robust.problem import condensed_covariances

@@ -25,7 +25,7 @@ from slam.io.g2o import read_g2o
 from slam.io.g2o_problem import classify_edges
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.gtsam_solver import optimize
-from slam.pose_graph.optimization.planar_or_spatial import SE2, compose, inverse
+from slam.pose_graph.optimization.lie_groups import SE2, compose, inverse
 from slam.pose_graph.robust.backends import BACK_ENDS, LoopProblem, solve
 from slam.report.style import new_figure, save_png, style_axes
 

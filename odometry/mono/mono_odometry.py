@@ -41,6 +41,7 @@ _MIN_SPEEDS, _MAX_SPEEDS = 2, 30  # measured motions of which the slowest counts
 _MIN_SURE, _TRANSLATION_SIGMAS = 50, 5.0
 # A rotation may leave this residual, in noise levels, to all but a few tracks: what is near shows a translation first.
 _MAX_HIDDEN, _MIN_TURNED = 4.0, 0.8
+_FEW_TRACKS = 0.25  # of the largest number: where fewer agree on a jump, they may be wrong together
 
 
 class MonoOdometry:
@@ -127,7 +128,7 @@ class MonoOdometry:
                 return self._accept(self._reference, located.followed, turned, adjust=False)
             reason = located.reason or self._weakness(located.estimate)
             if located.estimate is not None and not reason:
-                return self._accept(self._reference, located.followed, located.estimate)
+                return self._accept(self._reference, located.followed, self._doubt(located.estimate, expected))
             moved = self._find_depths(located.followed.tracks, expected)
             if moved is not None:
                 return self._accept_depths(self._reference, located.followed, moved)
@@ -174,6 +175,17 @@ class MonoOdometry:
         variance = self._config.covariance_scale * float(np.trace(estimate.covariance[3:, 3:]))
         limit = float(np.trace(self._extrapolation_covariance(1)[3:, 3:]))
         return None if variance < limit else _TOO_FAR
+
+    def _doubt(self, estimate: PoseEstimate, predicted: MotionPrediction | None) -> PoseEstimate:
+        """A measured pose; one far from the predicted pose by few points is as uncertain as the two differ."""
+        few = int(estimate.inliers.sum()) < _FEW_TRACKS * self._config.tracking.max_corners
+        if predicted is None or not few:
+            return estimate
+        T, T_predicted = estimate.T_first_second, predicted.T_reference_current
+        if not jump_reason(T, T_predicted, self._config.motion_checks, predicted.frames):
+            return estimate
+        variances = np.square(se3.log(se3.inverse(T_predicted) @ T)) / self._config.covariance_scale
+        return replace(estimate, covariance=estimate.covariance + np.diag(variances))
 
     def _turn(self, located: MonoTrackingResult, predicted: MotionPrediction | None) -> PoseEstimate | None:
         """Rotation since the last reference frame, where that explains all that is seen; else None."""

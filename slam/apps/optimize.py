@@ -17,7 +17,7 @@ from slam.io.g2o_problem import ClassifiedEdges, classify_edges
 from slam.io.metrics import write_metrics
 from slam.io.run_folder import RunFolder
 from slam.pipeline.provenance import peak_memory_mb, provenance
-from slam.pose_graph.optimization.planar_or_spatial import inverse
+from slam.pose_graph.optimization.lie_groups import inverse
 from slam.pose_graph.robust.backends import DEFAULT, BackEndResult, back_end, solve
 from slam.report.pose_graph_figure import draw_pose_graph
 from slam.report.style import save_png

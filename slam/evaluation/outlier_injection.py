@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from slam.errors import ConfigError
 from slam.pose_graph.optimization.edges import Edges, concatenate
-from slam.pose_graph.optimization.planar_or_spatial import inverse
+from slam.pose_graph.optimization.lie_groups import inverse
 from slam.pose_graph.robust.problem import LoopProblem
 
 Array = NDArray[np.float64]

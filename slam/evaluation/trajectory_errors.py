@@ -24,7 +24,7 @@ from odometry import se3
 from slam.datasets.time_sync import MAX_GAP_S, MAX_TIME_DIFFERENCE_S
 from slam.errors import DataError
 from slam.io.trajectory_reader import Trajectory
-from slam.pose_graph.optimization.planar_or_spatial import SE3, inverse
+from slam.pose_graph.optimization.lie_groups import SE3, inverse
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]

@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from slam.io.files import atomic_writer
 from slam.io.g2o_parser import UPPER, Kind, parse_g2o
 from slam.loop_closing.loop_closer import LoopClosure
-from slam.pose_graph.optimization.planar_or_spatial import planar_poses
+from slam.pose_graph.optimization.lie_groups import planar_poses
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import breadth_first_order
 from slam.errors import GraphError
 from slam.io.g2o import Graph
 from slam.pose_graph.optimization.edges import Edges
-from slam.pose_graph.optimization.planar_or_spatial import inverse
+from slam.pose_graph.optimization.lie_groups import inverse
 from slam.pose_graph.robust.problem import LoopProblem
 
 Array = NDArray[np.float64]

@@ -18,12 +18,13 @@ from slam.pose_graph.node_chain import NodeChain, NodeSpacing
 from slam.pose_graph.odometry_chain import OdometryChain, OdometryDriftModel, RelativeMotion, chain_motions
 from slam.pose_graph.online_loop_selection import LoopDecision, LoopEvent, LoopSelectionConfig, OnlineLoopSelector
 from slam.pose_graph.optimization.edges import from_measurements
+from slam.pose_graph.optimization.lie_groups import rigid_and_scale
 from slam.pose_graph.optimization.marginals import marginal_covariances
 from slam.pose_graph.optimization.sim3 import (
-    estimate_log_scales,
     in_common_scale,
-    refine_sim3,
     scale_variances,
+    similarity_loops,
+    similarity_motions,
 )
 from slam.pose_graph.robust import backends as back_ends
 from slam.pose_graph.robust.backends import GateResult, OptimizationResult
@@ -160,8 +161,9 @@ class PoseGraph:
         Beyond 1,000 frames they are computed for the frames of loops and some others, and interpolated; on a very long
         drive for a few hundred.
         """
-        loops = [self.config.with_noise_floor(self._loops[number]) for number in np.flatnonzero(optimized.kept)]
-        motions, bias_sigmas = self._with_drift(self._edges), self._chain.bias_sigmas()
+        edges, closures = self.in_common_scale(optimized.scales)
+        loops = [self.config.with_noise_floor(closures[number]) for number in np.flatnonzero(optimized.kept)]
+        motions, bias_sigmas = self._with_drift(edges), self._chain.bias_sigmas()
         if len(self) <= _MAX_GTSAM_POSES:
             return marginal_covariances(motions, loops, optimized.poses, bias_sigmas)
         errors = bias_sigmas[:, :, None] * np.eye(6)
@@ -184,18 +186,17 @@ class PoseGraph:
             ConfigError: there is no back end of this name.
         """
         start = time.perf_counter()
-        scales = self._scales()
-        result = back_ends.solve(self._problem(scales), robust)
-        poses, scales = self._refine_scales(result, scales)
-        problem = self._problem(scales)
+        problem = self._problem()
+        result = back_ends.solve(problem, robust)
+        poses, scales = rigid_and_scale(result.poses) if self.config.scale_drift else (result.poses, np.ones(len(self)))
         return OptimizationResult(
             poses=poses,
             weights=result.weights,
-            residuals=np.sqrt(problem.loops.chi2(poses)),
+            residuals=np.sqrt(problem.loops.chi2(result.poses)),
             kept=result.kept,
             reasons=result.reasons,
             error_initial=problem.error(result.kept, problem.start),
-            error_final=problem.error(result.kept, poses),
+            error_final=problem.error(result.kept, result.poses),
             seconds=time.perf_counter() - start,
             scales=scales,
         )
@@ -204,28 +205,18 @@ class PoseGraph:
         """Motions with their covariances, and loops, in one unit of length, by the scales (N,) of the frames."""
         return in_common_scale(self._edges, self._loops, scales)
 
-    def _scales(self) -> Array:
-        """Scale (N,) of each frame in that of the first, by the loops that measure it."""
-        steps = np.array([np.linalg.norm(T[:3, 3]) for T, _ in self._edges])
-        drift = self.config.scale_drift
-        return np.exp(estimate_log_scales(steps, self._loops, drift, scale_variances(self._edges, drift)))
-
-    def _refine_scales(self, result: back_ends.BackEndResult, scales: Array) -> tuple[Array, Array]:
-        """Poses and scales refined together in Sim(3) by the kept loops; unchanged where scale does not drift."""
-        kept = [loop for loop, keep in zip(self._loops, result.kept, strict=True) if keep]
-        if not self.config.scale_drift or not kept:
-            return result.poses, scales
-        floored = [self.config.with_noise_floor(loop) for loop in kept]
-        return refine_sim3(self._with_drift(self._edges), floored, result.poses, scales, self.config.scale_drift)
-
     def _with_drift(self, edges: list[tuple[Array, Array]]) -> list[tuple[Array, Array]]:
         """Motions with the random walk of the drift model added to their covariances."""
         return [(T, self.config.drift.of_motion(T, covariance)) for T, covariance in edges]
 
-    def _problem(self, scales: Array) -> back_ends.LoopProblem:
-        edges, closures = self.in_common_scale(scales)
-        floored = [self.config.with_noise_floor(loop) for loop in closures]
-        return _edges_of(self._with_drift(edges), floored, chain_motions([T for T, _ in edges]))
+    def _problem(self) -> back_ends.LoopProblem:
+        """Rigid motions, or similarities where the scale drifts."""
+        motions, floored = self._with_drift(self._edges), [self.config.with_noise_floor(loop) for loop in self._loops]
+        poses, drift = chain_motions([T for T, _ in self._edges]), self.config.scale_drift
+        if not drift:
+            return _edges_of(motions, floored, poses)
+        chain = similarity_motions(motions, scale_variances(self._edges, drift))
+        return back_ends.LoopProblem(chain, similarity_loops(floored), poses)
 
     def _check(self, closure: LoopClosure) -> None:
         if not 0 <= closure.match < closure.query < len(self):

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.pose_graph.optimization.planar_or_spatial import LieGroup, group_of, inverse
+from slam.pose_graph.optimization.lie_groups import LieGroup, group_of
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -18,7 +18,7 @@ Rows = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Edges:
-    """Measured relative poses, in the plane (n = 3, dof 3) or in space (n = 4, dof 6).
+    """Measured relative poses: in the plane (n = 3, dof 3), in space (n = 4, dof 6), or in space with a scale (dof 7).
 
     Attributes:
         first, second: (M,) rows of the two poses of each edge.
@@ -39,8 +39,8 @@ class Edges:
 
     @property
     def group(self) -> LieGroup:
-        """SE2 or SE3."""
-        return group_of(self.motions)
+        """SE2, SE3 or Sim3."""
+        return group_of(self.information.shape[-1])
 
     @cached_property
     def sqrt_information(self) -> Array:
@@ -55,6 +55,7 @@ class Edges:
 
     def errors(self, poses: Array) -> Array:
         """(M, dof) log of measured^-1 @ T_first_second at poses (N, n, n)."""
+        inverse = self.group.inverse
         relative = inverse(poses[self.first]) @ poses[self.second]
         return self.group.log(inverse(self.motions) @ relative)
 

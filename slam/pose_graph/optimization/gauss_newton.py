@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import SuperLU, splu
 
 from slam.pose_graph.optimization.edges import Edges
-from slam.pose_graph.optimization.planar_or_spatial import inverse
 
 Array = NDArray[np.float64]
 Reweight = Callable[[Array, int], Array]  # chi-squares (M,), number of the step -> weights (M,)
 # Jacobian (M, N dof), right-hand side (N dof,), dof -> solution (N dof,) of the normal equations
 NormalSolver = Callable[[sparse.csr_array, Array, int], Array]
 
-_DAMPING = 1e-9  # relative to the diagonal; poses that no weighted edge holds stay where they are
+_DAMPING = 1e-13  # relative to the diagonal; poses that no weighted edge holds stay where they are
 _MAX_HALVINGS = 4  # of a step that makes the fit worse
 _CG_TOLERANCE = 1e-5  # of the residual, relative to the right-hand side
 _MAX_CG_STEPS = 1000
@@ -135,7 +134,7 @@ def _jacobian(poses: Array, edges: Edges, weight: Array) -> sparse.csr_array:
     logarithm taken for the identity (docs/math.md).
     """
     dof, count = edges.group.dof, len(edges)
-    relative = inverse(poses[edges.second]) @ poses[edges.first]
+    relative = edges.group.inverse(poses[edges.second]) @ poses[edges.first]
     blocks = np.concatenate([-weight @ edges.group.adjoint(relative), weight], axis=2)
     ends = np.stack([edges.first, edges.second], axis=1)
     columns = (ends[:, :, None] * dof + np.arange(dof)).reshape(count, 1, 2 * dof)

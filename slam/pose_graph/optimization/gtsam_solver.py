@@ -1,4 +1,4 @@
-"""GTSAM behind NumPy arrays: factors of poses in space, and batch optimisation of edges in the plane and in space.
+"""GTSAM behind NumPy arrays: factors of poses in space, and batch optimisation of edges of any group.
 
 Keys are frame indices; Pose3's tangent space is that of this package (rotation first, right perturbation).
 """
@@ -12,10 +12,17 @@ from numpy.typing import NDArray
 from slam.errors import GraphError
 from slam.loop_closing.loop_closer import LoopClosure
 from slam.pose_graph.optimization.edges import Edges
-from slam.pose_graph.optimization.planar_or_spatial import planar_poses
+from slam.pose_graph.optimization.lie_groups import planar_poses, rigid_and_scale, similarities
 
 Array = NDArray[np.float64]
 ANCHOR_SIGMA = 1e-6  # rad and m; tight enough to hold the first pose, loose enough for the conditioning
+_PLANAR, _SPATIAL, _SIMILARITY = 3, 6, 7  # degrees of freedom of a pose
+_MAX_LOG_CHANGE = 3.0  # of a scale from a start near the minimum: a factor of 20
+_FACTORS = {
+    _PLANAR: (gtsam.PriorFactorPose2, gtsam.BetweenFactorPose2),
+    _SPATIAL: (gtsam.PriorFactorPose3, gtsam.BetweenFactorPose3),
+    _SIMILARITY: (gtsam.PriorFactorSimilarity3, gtsam.BetweenFactorSimilarity3),
+}
 
 
 def prior_factor(T_world_first: Array) -> gtsam.PriorFactorPose3:
@@ -69,27 +76,45 @@ def optimize(edges: Edges, start: Array) -> Array:
     """
     graph = _graph(edges, start[0])
     # Drifted odometry may lie in a local minimum that the chordal start, which needs no start, avoids.
-    starts = [_values(start), *_chordal_starts(graph, start, edges)]
-    return _poses(_levenberg_marquardt(graph, min(starts, key=graph.error)), start)
+    starts = [_values(start, edges.group.dof), *_chordal_starts(graph, start, edges)]
+    return _poses(_levenberg_marquardt(graph, min(starts, key=graph.error)), edges.group.dof)
 
 
 def refine(edges: Edges, start: Array) -> Array:
     """Poses (N, n, n) of least chi-square by Levenberg-Marquardt from a start (N, n, n) near the minimum.
 
+    Similarities stay as they are where the system cannot be solved or a scale runs away: steps of very different
+    lengths leave a scale free.
+
     Raises:
         GraphError: the edges leave poses undetermined.
     """
-    return _poses(_levenberg_marquardt(_graph(edges, start[0]), _values(start)), start)
+    dof = edges.group.dof
+    try:
+        found = _poses(_levenberg_marquardt(_graph(edges, start[0]), _values(start, dof)), dof)
+    except GraphError:
+        if dof != _SIMILARITY:
+            raise
+        return start
+    return start if dof == _SIMILARITY and _runs_away(found, start) else found
+
+
+def _runs_away(found: Array, start: Array) -> bool:
+    """Whether similarities (N, 4, 4) are not finite, or a scale is far from where it started."""
+    if not np.isfinite(found).all():
+        return True
+    changes = np.log(rigid_and_scale(found)[1] / rigid_and_scale(start)[1])
+    return not bool(np.abs(changes).max() < _MAX_LOG_CHANGE)
 
 
 def chordal_initialization(edges: Edges, start: Array) -> Array:
     """Poses (N, n, n) by solving for rotations first, without a start (Carlone et al., ICRA 2015; LAGO in the plane).
 
     Raises:
-        RuntimeError: GTSAM finds no spanning tree.
+        RuntimeError: GTSAM finds no spanning tree, or the poses have scales.
     """
     graph = _graph(edges, start[0])
-    return _poses(_chordal_values(graph, edges, start), start)
+    return _poses(_chordal_values(graph, edges, start), edges.group.dof)
 
 
 def _levenberg_marquardt(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
@@ -111,7 +136,10 @@ def _chordal_starts(graph: gtsam.NonlinearFactorGraph, start: Array, edges: Edge
 
 
 def _chordal_values(graph: gtsam.NonlinearFactorGraph, edges: Edges, start: Array) -> gtsam.Values:
-    if start.shape[-1] == 4:
+    dof = edges.group.dof
+    if dof == _SIMILARITY:
+        raise RuntimeError("GTSAM has no chordal initialisation of similarities")
+    if dof == _SPATIAL:
         return gtsam.InitializePose3.initialize(graph)
     diagonal = np.zeros_like(edges.information)
     index = np.arange(3)
@@ -121,33 +149,42 @@ def _chordal_values(graph: gtsam.NonlinearFactorGraph, edges: Edges, start: Arra
 
 
 def _graph(edges: Edges, first: Array) -> gtsam.NonlinearFactorGraph:
-    flat = first.shape[0] == 3
-    between = gtsam.BetweenFactorPose2 if flat else gtsam.BetweenFactorPose3
-    prior = gtsam.PriorFactorPose2 if flat else gtsam.PriorFactorPose3
-    noise = gtsam.noiseModel.Diagonal.Sigmas(np.full(edges.group.dof, ANCHOR_SIGMA))
+    dof = edges.group.dof
+    prior, between = _FACTORS[dof]
     graph = gtsam.NonlinearFactorGraph()
-    graph.add(prior(0, _gtsam_poses(first[None])[0], noise))
-    rows = zip(edges.first.tolist(), edges.second.tolist(), _gtsam_poses(edges.motions), edges.information, strict=True)
+    held = gtsam.noiseModel.Diagonal.Sigmas(np.full(dof, ANCHOR_SIGMA))
+    graph.add(prior(0, _gtsam_poses(first[None], dof)[0], held))
+    measured = _gtsam_poses(edges.motions, dof)
+    rows = zip(edges.first.tolist(), edges.second.tolist(), measured, edges.information, strict=True)
     for i, j, motion, information in rows:
         graph.add(between(i, j, motion, gtsam.noiseModel.Gaussian.Information(information)))
     return graph
 
 
-def _gtsam_poses(poses: Array) -> list[Any]:
-    if poses.shape[-1] == 4:
+def _gtsam_poses(poses: Array, dof: int) -> list[Any]:
+    if dof == _SPATIAL:
         return [gtsam.Pose3(T) for T in poses]
+    if dof == _SIMILARITY:  # GTSAM's takes p to scale * (R p + t), so its translation is in the camera's unit
+        rigid, scales = rigid_and_scale(poses)
+        return [gtsam.Similarity3(gtsam.Rot3(T[:3, :3]), T[:3, 3] / s, s) for T, s in zip(rigid, scales, strict=True)]
     angles = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
     return [gtsam.Pose2(x, y, a) for x, y, a in zip(poses[:, 0, 2], poses[:, 1, 2], angles, strict=True)]
 
 
-def _values(poses: Array) -> gtsam.Values:
+def _values(poses: Array, dof: int) -> gtsam.Values:
     values = gtsam.Values()
-    for key, pose in enumerate(_gtsam_poses(poses)):
+    for key, pose in enumerate(_gtsam_poses(poses, dof)):
         values.insert(key, pose)
     return values
 
 
-def _poses(values: gtsam.Values, like: Array) -> Array:
-    if like.shape[-1] == 3:
+def _poses(values: gtsam.Values, dof: int) -> Array:
+    if dof == _PLANAR:
         return planar_poses(gtsam.utilities.extractPose2(values))
-    return to_poses(values)
+    if dof == _SPATIAL:
+        return to_poses(values)
+    nodes = [values.atSimilarity3(key) for key in range(values.size())]
+    scales, poses = np.array([node.scale() for node in nodes]), np.tile(np.eye(4), (len(nodes), 1, 1))
+    poses[:, :3, :3] = [node.rotation().matrix() for node in nodes]
+    poses[:, :3, 3] = scales[:, None] * np.array([node.translation() for node in nodes])
+    return similarities(poses, scales)

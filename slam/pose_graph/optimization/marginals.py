@@ -25,7 +25,6 @@ from slam.loop_closing.loop_closer import LoopClosure
 from slam.pose_graph.optimization import gtsam_solver as factors
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.gauss_newton import factorize, factorize_jacobian, whitened_jacobian
-from slam.pose_graph.optimization.planar_or_spatial import inverse
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int32]
@@ -149,7 +148,7 @@ class Posterior:
 
         Scaled so that its inverse is unbiased (Hartlap et al., A&A 2007).
         """
-        relative = inverse(self.poses[edges.second]) @ self.poses[edges.first]
+        relative = edges.group.inverse(self.poses[edges.second]) @ self.poses[edges.first]
         moved = edges.group.adjoint(relative) @ self.samples[edges.first]
         difference = self.samples[edges.second] - moved
         return difference @ np.swapaxes(difference, 1, 2) / self._divisor

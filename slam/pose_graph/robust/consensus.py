@@ -96,6 +96,7 @@ class Consensus:
         fitted_scale: covariance scale of the residuals at the fit.
         rejections: (L,) how often each loop was accepted and then did not fit, or was not significant.
         suspensions: (L,) how often each loop was put aside because the others contradict it.
+        images: (N,) number of each pose in the recording, of which the condensed problem has but some.
         min_scale: covariance scale below which that of the residuals does not fall.
     """
 
@@ -106,6 +107,7 @@ class Consensus:
     fitted_scale: float
     rejections: Counts
     suspensions: Counts
+    images: Rows
     min_scale: float = 0.0
 
     @property
@@ -199,9 +201,8 @@ def _empty(screening: Screening) -> Consensus:
     count = len(problem.loops)
     none, never = np.zeros(count, dtype=bool), np.zeros(count, dtype=np.int64)
     min_scale = 0.0 if screening.condensed.is_exact else _MIN_LONG_SCALE_SHARE * screening.scale
-    return Consensus(
-        problem.start, none, screening.likelihood, screening.scale, screening.scale, never, never, min_scale
-    )
+    scale, images = screening.scale, screening.condensed.rows
+    return Consensus(problem.start, none, screening.likelihood, scale, scale, never, never, images, min_scale)
 
 
 def _converge(screening: Screening, state: Consensus) -> Consensus:
@@ -243,7 +244,8 @@ def _likely_in_pairs(state: Consensus, rows: Rows) -> Rows:
     log_ratio = state.likelihood.log_ratio_at(state.prediction_scale)[rows]
     log_pairs = 2.0 * np.log(max(len(rows), 1)) - np.log(2.0)
     rows = rows[np.argsort(-log_ratio, kind="stable")[:SEEDS]]
-    return rows[best_pair_log_ratio(state.likelihood, rows, state.prediction_scale) > MIN_LOG_RATIO + log_pairs]
+    best = best_pair_log_ratio(state.likelihood, rows, state.prediction_scale, state.images)
+    return rows[best > MIN_LOG_RATIO + log_pairs]
 
 
 def _challenged(screening: Screening, state: Consensus) -> Mask:

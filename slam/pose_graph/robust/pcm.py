@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.marginals import Posterior
-from slam.pose_graph.optimization.planar_or_spatial import inverse
 from slam.pose_graph.robust.likelihood_ratio import MIN_LOG_RATIO, LoopLikelihood, max_inlier_chi2
 
 Array = NDArray[np.float64]
@@ -113,10 +112,17 @@ def is_compatible(likelihood: LoopLikelihood, scale: float) -> Mask:
     return fits
 
 
-def best_pair_log_ratio(likelihood: LoopLikelihood, rows: Rows, scale: float) -> Array:
-    """(M,) log likelihood ratio of each loop (M rows) together with the best other one that is independent of it."""
+def best_pair_log_ratio(likelihood: LoopLikelihood, rows: Rows, scale: float, images: Rows) -> Array:
+    """(M,) log likelihood ratio of each loop (M rows) together with the best other one that is independent of it.
+
+    Args:
+        likelihood: likelihood ratio of all loops by the rest of the graph.
+        rows: (M,) rows of the loops.
+        scale: covariance scale.
+        images: (N,) number of each pose of the graph in the recording, of which the graph may have but some.
+    """
     log_ratio, grid = likelihood.log_ratio_at(scale)[rows], (len(rows), len(rows))
-    ends = np.column_stack([likelihood.loops.first[rows], likelihood.loops.second[rows]])
+    ends = images[np.column_stack([likelihood.loops.first[rows], likelihood.loops.second[rows]])]
     independent = np.abs(ends[:, None] - ends).min(axis=2) > _MIN_INDEPENDENT_POSES
     a, b = np.nonzero(independent)
     given = np.full(grid, -np.inf)
@@ -143,7 +149,7 @@ def _cycle(posterior: Posterior, loops: Edges, a: Rows, b: Rows) -> tuple[Array,
     measurements and that of the four poses, whose correlations the samples of the posterior carry.
     """
     one, other = loops[a], loops[b]
-    poses, samples, adjoint = posterior.poses, posterior.samples, loops.group.adjoint
+    poses, samples, adjoint, inverse = posterior.poses, posterior.samples, loops.group.adjoint, loops.group.inverse
     T_first_first = inverse(poses[one.first]) @ poses[other.first]
     T_second_second = inverse(poses[other.second]) @ poses[one.second]
     T_other_end = other.motions @ T_second_second

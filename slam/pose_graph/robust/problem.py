@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from slam.pose_graph.optimization.edges import Edges, concatenate
 from slam.pose_graph.optimization.gauss_newton import factorize
 from slam.pose_graph.optimization.marginals import marginals_by_factors
-from slam.pose_graph.optimization.planar_or_spatial import inverse
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -97,10 +96,10 @@ class CondensedProblem:
         """Poses (N, n, n) of the whole problem from those that stayed (K, n, n); corrections are interpolated."""
         if len(self.rows) == len(self.whole):
             return poses
-        correction = poses @ inverse(self.whole[self.rows])
-        at, share = self._intervals
         group = self.problem.trusted.group
-        change = group.log(inverse(correction[at]) @ correction[at + 1])
+        correction = poses @ group.inverse(self.whole[self.rows])
+        at, share = self._intervals
+        change = group.log(group.inverse(correction[at]) @ correction[at + 1])
         return np.asarray(correction[at] @ group.exp(share[:, None] * change) @ self.whole)
 
     def expand_covariances(self, covariances: Array) -> Array:
@@ -109,10 +108,10 @@ class CondensedProblem:
         They are interpolated in the frame of the first pose: there the covariance of a chain of poses grows by
         a share with each of them.
         """
-        adjoint, (at, share) = self.problem.trusted.group.adjoint, self._intervals
-        common = _rotate(adjoint(self.whole[self.rows]), covariances)
+        group, (at, share) = self.problem.trusted.group, self._intervals
+        common = _rotate(group.adjoint(self.whole[self.rows]), covariances)
         between = common[at] + share[:, None, None] * (common[at + 1] - common[at])
-        return _rotate(adjoint(inverse(self.whole)), between)
+        return _rotate(group.adjoint(group.inverse(self.whole)), between)
 
     def place_modes(self, kept: Mask, poses: Array) -> sparse.csr_array:
         """Basis (N dof, K dof) of rigid motions of K places, interpolated along all poses (N, n, n).
@@ -128,7 +127,7 @@ class CondensedProblem:
             place = place[place]
         place = np.unique(place, return_inverse=True)[1]
         at, share = self._intervals
-        Ad, dof, row = group.adjoint(inverse(poses)), group.dof, np.arange(len(poses))
+        Ad, dof, row = group.adjoint(group.inverse(poses)), group.dof, np.arange(len(poses))
         blocks = [(1.0 - share)[:, None, None] * Ad, share[:, None, None] * Ad]
         modes = [
             sparse.bsr_array(
@@ -210,7 +209,7 @@ def _move_ends(loops: Edges, steps: Edges, poses: Array, rows: Rows) -> Edges:
     The covariance of the steps on the way is added to that of the loop.
     """
     first, second = (rows[_nearest(rows, ends)] for ends in (loops.first, loops.second))
-    adjoint = loops.group.adjoint
+    adjoint, inverse = loops.group.adjoint, loops.group.inverse
     # Errors of steps add up in the frame of the first pose, so that of any way is a difference of two sums.
     Ad = adjoint(poses[1:])
     sums = np.concatenate([np.zeros_like(Ad[:1]), np.cumsum(_rotate(Ad, steps.covariance), axis=0)])
@@ -231,6 +230,7 @@ def _move_ends(loops: Edges, steps: Edges, poses: Array, rows: Rows) -> Edges:
 def _compose_steps(steps: Edges, poses: Array, rows: Rows) -> Edges:
     """Edges between successive rows of the poses (N, n, n) that N - 1 steps lead to."""
     ends = np.repeat(rows[1:], np.diff(rows))
+    inverse = steps.group.inverse
     Ad = steps.group.adjoint(inverse(poses[ends]) @ poses[1:])
     covariance = np.add.reduceat(_rotate(Ad, steps.covariance), rows[:-1], axis=0)
     at = np.arange(len(rows) - 1)
@@ -249,7 +249,7 @@ def condensed_covariances(problem: LoopProblem, errors: Array) -> Array:
     if not small.is_exact:
         share = _share_of_information(before, loops, small.rows)
         loops = replace(loops, information=loops.information * share[:, None, None])
-    adjoint, rows = trusted.group.adjoint, small.rows
+    adjoint, inverse, rows = trusted.group.adjoint, trusted.group.inverse, small.rows
     moved = adjoint(poses[1:]) @ errors
     sums = np.concatenate([np.zeros_like(moved[:1]), np.cumsum(moved, axis=0)])  # in the frame of the first pose
     of_steps = adjoint(inverse(poses[rows[1:]])) @ np.diff(sums[rows], axis=0)

@@ -7,6 +7,9 @@ import pytest
 
 from odometry import MonoOdometry, se3
 from odometry.camera import StereoCamera
+from odometry.mono.mono_config import MonoOdometryConfig
+from odometry.mono.motion_only_bundle_adjustment import PoseEstimate
+from odometry.motion_checks import MotionPrediction
 
 AHEAD = se3.exp(np.array([0.002, 0.004, -0.001, 0.03, -0.01, 0.4]))
 
@@ -96,3 +99,15 @@ def test_a_lost_camera_is_found_again_in_its_own_map(camera, world):
     T[:3, 3] /= unit
     assert np.linalg.norm((off @ T)[:3, 3]) < 0.15
     assert se3.angle(off @ T) < 0.01
+
+
+@pytest.mark.parametrize(("tracks", "angle_rad", "is_doubted"), [(60, 0.4, True), (60, 0.01, False), (300, 0.4, False)])
+def test_a_jump_by_few_points_is_as_uncertain_as_it_differs_from_the_prediction(camera, tracks, angle_rad, is_doubted):
+    """Frames may be missing, or few points may be wrong together: loops decide which, if they can."""
+    odometry = MonoOdometry(camera)
+    inliers = np.ones(tracks, bool)
+    measured = PoseEstimate(AHEAD @ turn(angle_rad), 1e-8 * np.eye(6), inliers, 0.2, 0.2, np.zeros(tracks))
+    doubted = odometry._doubt(measured, MotionPrediction(AHEAD))
+    deviation = np.sqrt(MonoOdometryConfig().covariance_scale * doubted.covariance[1, 1])
+    assert deviation == pytest.approx(angle_rad if is_doubted else 3e-4, rel=0.01)
+    np.testing.assert_array_equal(doubted.T_first_second, measured.T_first_second)

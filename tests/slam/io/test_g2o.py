@@ -13,7 +13,7 @@ from slam.io.g2o import Graph, chain_graph, read_g2o, write_g2o
 from slam.io.g2o_problem import classify_edges
 from slam.loop_closing.loop_closer import LoopClosure
 from slam.pose_graph.optimization.edges import Edges
-from slam.pose_graph.optimization.planar_or_spatial import SE2, inverse, planar_poses
+from slam.pose_graph.optimization.lie_groups import SE2, inverse, planar_poses
 
 RNG_SEED = 5
 IDENTITY = "0 0 0 0 0 0 1"

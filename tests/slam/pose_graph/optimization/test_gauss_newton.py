@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.gauss_newton import irls
 from slam.pose_graph.optimization.gtsam_solver import chordal_initialization, optimize
+from slam.pose_graph.optimization.lie_groups import SE2, SE3, LieGroup, Sim3, compose
 from slam.pose_graph.optimization.marginals import sample_posterior
-from slam.pose_graph.optimization.planar_or_spatial import SE2, SE3, LieGroup, compose, inverse
 
-GROUPS: list[LieGroup] = [SE2(), SE3()]
+GROUPS: list[LieGroup] = [SE2(), SE3(), Sim3()]
 
 
 def ring(group: LieGroup, count: int = 30, noise: float = 0.01, seed: int = 0) -> tuple[Edges, np.ndarray]:
@@ -23,7 +23,7 @@ def ring(group: LieGroup, count: int = 30, noise: float = 0.01, seed: int = 0) -
     first = np.r_[np.arange(count - 1), np.arange(0, count - 10, 3)]
     second = np.r_[np.arange(1, count), np.arange(10, count, 3)]
     errors = group.exp(noise * rng.normal(size=(len(first), group.dof)))
-    motions = inverse(poses[first]) @ poses[second] @ errors
+    motions = group.inverse(poses[first]) @ poses[second] @ errors
     return Edges(first, second, motions, np.tile(np.eye(group.dof) / noise**2, (len(first), 1, 1))), poses
 
 
@@ -46,7 +46,7 @@ def test_the_adjoint_moves_a_perturbation_to_the_other_side(group: LieGroup, see
 @pytest.mark.parametrize("group", GROUPS)
 def test_the_inverse_cancels(group: LieGroup) -> None:
     T = group.exp(np.random.default_rng(1).normal(size=(5, group.dof)))
-    np.testing.assert_allclose(inverse(T) @ T, np.tile(np.eye(group.size), (5, 1, 1)), atol=1e-14)
+    np.testing.assert_allclose(group.inverse(T) @ T, np.tile(np.eye(group.size), (5, 1, 1)), atol=1e-14)
 
 
 @pytest.mark.parametrize("group", GROUPS)
@@ -78,7 +78,7 @@ def test_samples_spread_as_the_marginals_of_a_chain(group: LieGroup) -> None:
     ends = Edges(np.array([0]), np.array([5]), np.eye(group.size)[None], np.eye(group.dof)[None])
     expected = np.zeros((group.dof, group.dof))
     for k in range(5):
-        Ad = group.adjoint(inverse(true[5]) @ true[k + 1])
+        Ad = group.adjoint(group.inverse(true[5]) @ true[k + 1])
         expected += Ad @ chain.covariance[k] @ Ad.T
     found = sample_posterior(true, chain).relative_covariance(ends)[0]
     # 48 samples: a variance is within a factor of two of the truth, ten standard errors of its logarithm apart
@@ -87,7 +87,7 @@ def test_samples_spread_as_the_marginals_of_a_chain(group: LieGroup) -> None:
     assert (ratios < 3.0).all()
 
 
-@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize("group", GROUPS[:2])  # GTSAM has none of similarities
 def test_chordal_initialization_does_not_depend_on_the_start(group: LieGroup) -> None:
     edges, true = ring(group, noise=1e-3)
     lost = np.tile(np.eye(group.size), (len(true), 1, 1))

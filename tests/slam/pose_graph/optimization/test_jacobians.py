@@ -11,10 +11,10 @@ from slam.loop_closing.relative_pose import RelativePoseConfig, _pixel_jacobian,
 from slam.pose_graph.odometry_chain import OdometryChain, OdometryDriftModel
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.gauss_newton import jacobian_of_errors, whitened_jacobian
-from slam.pose_graph.optimization.planar_or_spatial import SE2, SE3, LieGroup, inverse
+from slam.pose_graph.optimization.lie_groups import SE2, SE3, LieGroup, Sim3
 from slam.pose_graph.robust.consensus import _bends
 
-GROUPS: dict[str, LieGroup] = {"SE(2)": SE2(), "SE(3)": SE3()}
+GROUPS: dict[str, LieGroup] = {"SE(2)": SE2(), "SE(3)": SE3(), "Sim(3)": Sim3()}
 CAMERA = StereoCamera(fx=700.0, fy=710.0, cx=600.0, cy=180.0, baseline=0.54, width=1200, height=370)
 CONFIG = RelativePoseConfig(sigma_px=0.4, sigma_disparity_px=0.7)
 T_A_B = se3.exp(np.array([0.02, -0.08, 0.01, 0.4, -0.1, 1.2]))
@@ -33,7 +33,7 @@ def graph(group: LieGroup, residual: float = 0.0) -> tuple[Edges, np.ndarray]:
     poses = group.exp(rng.normal(size=(5, group.dof)))
     ends = np.array([[0, 1], [1, 2], [2, 3], [3, 4], [0, 3], [4, 1]])
     errors = group.exp(residual * rng.normal(size=(len(ends), group.dof)))
-    motions = inverse(poses[ends[:, 0]]) @ poses[ends[:, 1]] @ errors
+    motions = group.inverse(poses[ends[:, 0]]) @ poses[ends[:, 1]] @ errors
     roots = rng.normal(size=(len(ends), group.dof, group.dof)) + 3 * np.eye(group.dof)
     return Edges(ends[:, 0], ends[:, 1], motions, roots @ np.swapaxes(roots, 1, 2)), poses
 

@@ -13,7 +13,7 @@ from slam.io.g2o import read_g2o
 from slam.io.g2o_problem import classify_edges
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.gtsam_solver import optimize
-from slam.pose_graph.optimization.planar_or_spatial import SE2, SE3, LieGroup, compose, inverse
+from slam.pose_graph.optimization.lie_groups import SE2, SE3, LieGroup, compose, inverse
 from slam.pose_graph.robust.backends import BACK_ENDS, LoopProblem, dcs, huber, solve, switchable
 from slam.pose_graph.robust.gnc import gnc_tls_weights
 from slam.pose_graph.robust.pcm import greedy_max_weight_clique

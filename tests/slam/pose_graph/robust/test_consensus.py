@@ -7,7 +7,7 @@ import pytest
 
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.gtsam_solver import optimize, refine
-from slam.pose_graph.optimization.planar_or_spatial import SE2, compose, inverse
+from slam.pose_graph.optimization.lie_groups import SE2, compose, inverse
 from slam.pose_graph.robust.consensus import conflicting_loops
 from slam.pose_graph.robust.likelihood_ratio import estimate_student_dof, loop_likelihood
 from slam.pose_graph.robust.pcm import best_pair_log_ratio, contradicted_by_neighbors, pairwise_consistency
@@ -57,12 +57,14 @@ def test_two_loops_far_from_the_map_need_not_contradict_each_other() -> None:
 
 def test_a_pair_counts_only_if_its_loops_are_far_apart() -> None:
     problem = laps({77: 4.0})
-    likelihood = loop_likelihood(problem.start, problem.trusted, problem.loops)
-    together = best_pair_log_ratio(likelihood, np.array([0, 2, 70, 77]), 1.0)
+    likelihood, images = loop_likelihood(problem.start, problem.trusted, problem.loops), np.arange(len(problem.start))
+    together = best_pair_log_ratio(likelihood, np.array([0, 2, 70, 77]), 1.0, images)
     log_ratio_at_fit = likelihood.log_ratio_at(1.0)[[0, 2, 70, 77]]
     assert (together[:3] > log_ratio_at_fit[:3] + 3.0).all()
     assert together[3] < together[2] - 3.0
-    assert np.isneginf(best_pair_log_ratio(likelihood, np.arange(20), 1.0)).all()
+    assert np.isneginf(best_pair_log_ratio(likelihood, np.arange(20), 1.0, images)).all()
+    # The same loops in a recording of ten times as many images, of which the graph has one in ten.
+    assert np.isfinite(best_pair_log_ratio(likelihood, np.arange(20), 1.0, 10 * images)).all()
 
 
 def test_a_left_out_loop_identifies_the_false_loop_that_excludes_it() -> None:

@@ -12,8 +12,8 @@ from slam.pose_graph.optimization import gauss_newton
 from slam.pose_graph.optimization.edges import Edges, concatenate
 from slam.pose_graph.optimization.gauss_newton import factorize_jacobian
 from slam.pose_graph.optimization.gtsam_solver import optimize
+from slam.pose_graph.optimization.lie_groups import SE2, SE3, LieGroup, compose, inverse
 from slam.pose_graph.optimization.marginals import marginals_by_factors
-from slam.pose_graph.optimization.planar_or_spatial import SE2, SE3, LieGroup, compose, inverse
 from slam.pose_graph.robust import pcm, problem
 from slam.pose_graph.robust.backends import BACK_ENDS, DEFAULT, LoopProblem, solve
 from slam.pose_graph.robust.covariance_calibration import screen

@@ -7,7 +7,7 @@ import pytest
 
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.gtsam_solver import optimize
-from slam.pose_graph.optimization.planar_or_spatial import SE2, SE3, LieGroup, compose, inverse
+from slam.pose_graph.optimization.lie_groups import SE2, SE3, LieGroup, compose, inverse
 from slam.pose_graph.robust.problem import LoopProblem, condense
 
 
