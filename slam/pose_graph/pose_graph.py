@@ -28,7 +28,7 @@ from slam.pose_graph.optimization.sim3 import (
 )
 from slam.pose_graph.robust import backends as back_ends
 from slam.pose_graph.robust.backends import GateResult, OptimizationResult
-from slam.pose_graph.robust.problem import condensed_covariances
+from slam.pose_graph.robust.problem import OnlineMap, condensed_covariances
 
 Array = NDArray[np.float64]
 
@@ -214,7 +214,8 @@ class PoseGraph:
         motions, floored = self._with_drift(self._edges), [self.config.with_noise_floor(loop) for loop in self._loops]
         poses, drift = chain_motions([T for T, _ in self._edges]), self.config.scale_drift
         if not drift:
-            return _edges_of(motions, floored, poses)
+            used = np.array([self._selector.is_used(number) for number in range(len(self._loops))], dtype=bool)
+            return replace(_edges_of(motions, floored, poses), online=OnlineMap(self.poses(), used))
         chain = similarity_motions(motions, scale_variances(self._edges, drift))
         return back_ends.LoopProblem(chain, similarity_loops(floored), poses)
 

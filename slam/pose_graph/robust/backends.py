@@ -168,9 +168,10 @@ def _pcm(problem: LoopProblem, screening: Screening) -> BackEndResult:
 
 def _pcm_gnc(problem: LoopProblem, screening: Screening) -> BackEndResult:
     """Loops accepted by likelihood ratio and pairwise consistency, misfits removed by GNC, until none follows."""
-    consensus = grow_consensus(screening)
+    is_exact = screening.condensed.is_exact
+    consensus = grow_consensus(screening, None if is_exact else problem.online)
     poses = screening.condensed.expand(consensus.poses)
-    if screening.condensed.is_exact:
+    if is_exact:
         return _fit_nearby(problem, consensus.kept, poses)
     return _without_misfits(problem, screening.condensed, consensus, poses)
 

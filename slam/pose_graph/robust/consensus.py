@@ -47,7 +47,7 @@ from slam.pose_graph.robust.pcm import (
     is_compatible,
     pairwise_consistent,
 )
-from slam.pose_graph.robust.problem import LoopProblem
+from slam.pose_graph.robust.problem import LoopProblem, OnlineMap
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -126,9 +126,16 @@ class Consensus:
         return float(max(self.fitted_scale, self.fitted_scale**share * self.initial_scale ** (1.0 - share)))
 
 
-def grow_consensus(screening: Screening) -> Consensus:
-    """Grow the set of loops that agree with the trusted edges and with one another, on the condensed problem."""
-    state = _converge(screening, _empty(screening))
+def grow_consensus(screening: Screening, online: OnlineMap | None = None) -> Consensus:
+    """Grow the set of loops that agree with the trusted edges and with one another, on the condensed problem.
+
+    It begins without any loop, or with the online map: after a hundred kilometres odometry may stand on its head, and
+    no loop there agrees with it.
+    """
+    state = _empty(screening)
+    if online is not None:
+        state = fit(screening, replace(state, poses=online.poses[screening.condensed.rows]), online.used)
+    state = _converge(screening, state)
     challenged = _challenged(screening, state)
     if challenged.any():
         state = _converge(screening, fit(screening, state, state.kept & ~challenged))

@@ -34,6 +34,19 @@ _MAX_SPACING = 10  # poses from one that stays to the next, so that the shape of
 
 
 @dataclass(frozen=True)
+class OnlineMap:
+    """What is known before the back end begins: the map that was made while driving.
+
+    Attributes:
+        poses: (N, n, n) online poses, metres.
+        used: (L,) bool, the loops that the online map uses.
+    """
+
+    poses: Array
+    used: Mask
+
+
+@dataclass(frozen=True)
 class LoopProblem:
     """Trusted edges that connect all poses, and loops, some of them possibly false.
 
@@ -41,11 +54,13 @@ class LoopProblem:
         trusted: edges such as odometry that are taken to be right; without them the graph falls apart.
         loops: L edges, some of them false.
         start: (N, n, n) poses that the trusted edges lead to, metres; the first one is held.
+        online: the map made while driving, from which the decisions on a long drive begin; None if there is none.
     """
 
     trusted: Edges
     loops: Edges
     start: Array
+    online: OnlineMap | None = None
 
     def edges_with(self, chosen: Mask) -> Edges:
         """Trusted edges, then the chosen loops (L,) bool."""

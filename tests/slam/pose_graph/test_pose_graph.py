@@ -16,6 +16,7 @@ from slam.pose_graph.node_chain import NodeSpacing
 from slam.pose_graph.odometry_chain import OdometryDriftModel
 from slam.pose_graph.online_loop_selection import LoopSelectionConfig
 from slam.pose_graph.pose_graph import PoseGraph, PoseGraphConfig
+from slam.pose_graph.robust import backends as back_ends
 from slam.pose_graph.robust.backends import BACK_ENDS
 
 from ..laps import LOOP_COVARIANCE, STEP_COVARIANCE, Drive, false_loops, laps, loop_between, settled
@@ -123,6 +124,19 @@ def test_errors_that_each_lap_repeats_do_not_shut_the_gate() -> None:
     assert not graph._compare(true, by_odometry).passed  # by odometry alone no drift explains it any more
     wrong = replace(true, T_match_query=true.T_match_query @ se3.exp(np.array([0, 0, 0, 15.0, 0, 0])))
     assert not graph._gate(wrong).passed
+
+
+def test_the_batch_of_a_long_drive_begins_with_the_map_made_online(
+    drive: Drive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    graph, problems = drive.graph(), []
+    solve = back_ends.solve
+    monkeypatch.setattr(back_ends, "solve", lambda problem, name: problems.append(problem) or solve(problem, name))
+    graph.optimize()
+    np.testing.assert_array_equal(problems[0].online.poses, graph.poses())
+    used = [graph._selector.is_used(number) for number in range(len(graph.loops))]
+    assert problems[0].online.used.tolist() == used
+    assert sum(used) > len(used) / 2
 
 
 def test_a_loop_from_the_wrong_street_fails_the_gate() -> None:

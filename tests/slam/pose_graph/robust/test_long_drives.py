@@ -17,7 +17,7 @@ from slam.pose_graph.optimization.marginals import marginals_by_factors
 from slam.pose_graph.robust import pcm, problem
 from slam.pose_graph.robust.backends import BACK_ENDS, DEFAULT, LoopProblem, solve
 from slam.pose_graph.robust.covariance_calibration import screen
-from slam.pose_graph.robust.problem import condense, condensed_covariances
+from slam.pose_graph.robust.problem import OnlineMap, condense, condensed_covariances
 
 from ...laps import laps
 
@@ -131,6 +131,23 @@ def test_loops_that_agree_far_better_than_stated_do_not_forbid_the_drift_of_odom
     steps = inverse(poses[:-1]) @ poses[1:] @ drift[np.arange(COUNT - 1) % LAP]
     drive = LoopProblem(replace(clean.trusted, motions=steps), exact, compose(np.eye(group.size), steps))
     assert solve(drive).kept.mean() > 0.995
+
+
+@pytest.mark.usefixtures("few_poses")
+def test_a_long_drive_whose_odometry_turns_over_is_decided_from_the_online_map() -> None:
+    """An error that each lap repeats rolls the camera over twice: hardly a loop agrees with odometry."""
+    clean, poses = long_drive(SE3()), route(SE3())
+    roll = SE3().exp(np.array([[0.0, 0.0, 4.0 * np.pi / COUNT, 0.0, 0.0, 0.0]]))[0]
+    trusted = replace(clean.trusted, motions=clean.trusted.motions @ roll)
+    drive = replace(with_false(clean), trusted=trusted, start=compose(np.eye(4), trusted.motions))
+    is_true = np.arange(len(drive.loops)) < len(clean.loops)
+    used = is_true & (np.arange(len(is_true)) % 5 > 0)
+    used[len(clean.loops) + 3] = True  # the online map may use a false loop
+    result = solve(replace(drive, online=OnlineMap(poses, used)), DEFAULT)
+    assert result.kept[is_true].mean() > 0.99
+    assert not result.kept[~is_true].any()
+    assert np.linalg.norm(result.poses[:, :3, 3] - poses[:, :3, 3], axis=1).max() < 1.0
+    assert solve(drive, DEFAULT).kept[is_true].mean() < 0.5  # the control: from odometry
 
 
 @pytest.mark.parametrize("group", [SE2(), SE3()])
