@@ -2,7 +2,7 @@
 
 Each loop is a CANDIDATE, KEPT or EXCLUDED. The algorithm, in pseudo-code (mathematics: docs/math.md):
 
-    kept = {}
+    kept = {}                                         # on a long drive: the loops that the online map uses
     repeat:                                           # converge
         new   = propose(candidates)                   # most likely by the map, pairwise consistent
         wrong = reject(kept)                          # contradicted by the map without them
