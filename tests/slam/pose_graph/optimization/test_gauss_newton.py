@@ -87,6 +87,19 @@ def test_samples_spread_as_the_marginals_of_a_chain(group: LieGroup) -> None:
     assert (ratios < 3.0).all()
 
 
+@pytest.mark.parametrize("group", GROUPS)
+def test_what_follows_an_edge_of_which_nothing_is_known_is_as_uncertain(group: LieGroup) -> None:
+    """Hundreds of certain edges after it do not hold the poses where they are."""
+    count = 300
+    information = np.tile(np.eye(group.dof) * 1e8, (count, 1, 1))
+    information[0] = np.eye(group.dof) / 4.0
+    at, steps = np.arange(count), np.tile(np.eye(group.size), (count, 1, 1))
+    chain = Edges(at, at + 1, steps, information)
+    ends = Edges(np.array([0]), np.array([count]), steps[:1], information[:1])
+    found = sample_posterior(compose(np.eye(group.size), steps), chain).relative_covariance(ends)[0]
+    assert (np.diag(found) > 2.0).all()
+
+
 @pytest.mark.parametrize("group", GROUPS[:2])  # GTSAM has none of similarities
 def test_chordal_initialization_does_not_depend_on_the_start(group: LieGroup) -> None:
     edges, true = ring(group, noise=1e-3)

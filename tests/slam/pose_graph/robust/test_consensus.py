@@ -91,3 +91,13 @@ def test_the_better_start_is_taken() -> None:
     best = edges.chi2(refine(edges, problem.start)).sum()
     lost = replace(problem, start=np.tile(np.eye(3), (len(problem.start), 1, 1))).start
     assert edges.chi2(optimize(edges, lost)).sum() == pytest.approx(best, rel=1e-4)
+
+
+def test_a_prediction_wider_than_the_map_says_nothing_for_or_against_a_loop() -> None:
+    problem = laps({})
+    likelihood = loop_likelihood(problem.start, problem.trusted, problem.loops)
+    widths = np.array([-20.0, 0.0, 50.0, 200.0])  # log-determinants of the covariance
+    centres = likelihood.log_ratio(np.zeros(4), widths, 1.0)
+    assert centres[0] > centres[1] > 0.0
+    np.testing.assert_allclose(centres[2:], 0.0, atol=1e-9)
+    assert (likelihood.log_ratio(np.full(4, 9.0), widths, 1.0) < centres - 1.0).all()
