@@ -128,7 +128,9 @@ class MonoOdometry:
                 return self._accept(self._reference, located.followed, turned, adjust=False)
             reason = located.reason or self._weakness(located.estimate)
             if located.estimate is not None and not reason:
-                return self._accept(self._reference, located.followed, self._doubt(located.estimate, expected))
+                return self._accept(
+                    self._reference, located.followed, self._add_jump_variance(located.estimate, expected)
+                )
             moved = self._find_depths(located.followed.tracks, expected)
             if moved is not None:
                 return self._accept_depths(self._reference, located.followed, moved)
@@ -176,7 +178,7 @@ class MonoOdometry:
         limit = float(np.trace(self._extrapolation_covariance(1)[3:, 3:]))
         return None if variance < limit else _TOO_FAR
 
-    def _doubt(self, estimate: PoseEstimate, predicted: MotionPrediction | None) -> PoseEstimate:
+    def _add_jump_variance(self, estimate: PoseEstimate, predicted: MotionPrediction | None) -> PoseEstimate:
         """A measured pose; one far from the predicted pose by few points is as uncertain as the two differ."""
         few = int(estimate.inliers.sum()) < _FEW_TRACKS * self._config.tracking.max_corners
         if predicted is None or not few:
