@@ -47,6 +47,11 @@ class LieGroup(Protocol):
         """Translation part of a tangent vector."""
         ...
 
+    @property
+    def volume_of_rotations(self) -> float:
+        """Volume of all rotations, radians; of a similarity also of the scales that a false loop may have."""
+        ...
+
     def exp(self, xi: Array) -> Array:
         """Motions (M, size, size) of tangent vectors (M, dof)."""
         ...
@@ -69,6 +74,7 @@ class SE2:
 
     size, dof = 3, 3
     translation, rotation = slice(0, 2), slice(2, 3)
+    volume_of_rotations = 2.0 * np.pi
 
     def exp(self, xi: Array) -> Array:
         """Motions (M, 3, 3) of tangent vectors (M, 3)."""
@@ -106,6 +112,7 @@ class SE3:
 
     size, dof = 4, 6
     rotation, translation = slice(0, 3), slice(3, 6)
+    volume_of_rotations = 8.0 * np.pi**2
 
     def exp(self, xi: Array) -> Array:
         """Motions (M, 4, 4) of tangent vectors (M, 6)."""
@@ -132,6 +139,7 @@ class Sim3:
 
     size, dof = 4, 7
     rotation, translation = slice(0, 3), slice(3, 6)
+    volume_of_rotations = SE3.volume_of_rotations * 2.0 * np.log(2.0)  # scales within a factor of two either way
 
     def exp(self, xi: Array) -> Array:
         """Similarities (M, 4, 4) of tangent vectors (M, 7)."""

@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from slam.errors import ConfigError, GraphError
 from slam.pose_graph.optimization.gauss_newton import IrlsSchedule, conjugate_gradients, irls
 from slam.pose_graph.optimization.gtsam_solver import optimize, refine
+from slam.pose_graph.optimization.lie_groups import similarities
 from slam.pose_graph.robust.consensus import Consensus, fitting_loops, grow_consensus, outlying_loops
 from slam.pose_graph.robust.covariance_calibration import Screening, screen
 from slam.pose_graph.robust.gnc import gnc, least_squares
@@ -91,9 +92,7 @@ class OptimizationResult:
     @property
     def similarities(self) -> Array:
         """(N, 4, 4) similarities that take points from a camera, in its own unit, to the world."""
-        out = self.poses.copy()
-        out[:, :3, :3] *= self.scales[:, None, None]
-        return out
+        return similarities(self.poses, self.scales)
 
 
 def huber(chi2: Array, limit: float) -> Array:

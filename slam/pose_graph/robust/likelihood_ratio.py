@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.special import betaincinv, gammainccinv, gammaln
 
 from slam.pose_graph.optimization.edges import Edges
+from slam.pose_graph.optimization.lie_groups import LieGroup
 from slam.pose_graph.optimization.marginals import Posterior, sample_posterior
 
 Array = NDArray[np.float64]
@@ -39,7 +40,6 @@ _MAX_OWN_SHARE = 0.5  # of the information about a loop: the other loops have as
 _MIN_COVARIANCE_LEFT = 0.1
 _MIN_SIDE_VARIANCE = 1e-3  # of the thinnest side of a map, relative to the widest: a flat map has volume too
 # Of 144 graphs with few true loops 6 keep a false one at this rate, and 16 at 0.05.
-_SIMILARITY, _MAX_SCALE_RATIO = 7, 2.0  # degrees of freedom, and the scale of a false loop either way
 FALSE_DISCOVERY_RATE = 0.01  # expected share of false loops among those kept
 STRICT_FALSE_DISCOVERY_RATE = 0.25 * FALSE_DISCOVERY_RATE  # for loops that have failed a first test
 _NULL_SAMPLE = 3  # loops: the best of those left out, from which the number of false ones follows
@@ -174,7 +174,7 @@ def loop_likelihood(poses: Array, support: Edges, loops: Edges) -> LoopLikelihoo
     """Likelihood of loops at poses (N, n, n) by the posterior of the edges that support these."""
     posterior = sample_posterior(poses, support)
     covariance = posterior.relative_covariance(loops)
-    return LoopLikelihood(loops, loops.errors(poses), covariance, log_volume(poses, loops.group.dof), posterior)
+    return LoopLikelihood(loops, loops.errors(poses), covariance, log_volume(poses, loops.group), posterior)
 
 
 def _mahalanobis(covariance: Array, errors: Array) -> Array:
@@ -198,19 +198,16 @@ def max_true_chi2(dof: int) -> float:
     return _TAIL_DOF * (1.0 / float(betaincinv(_TAIL_DOF / 2, dof / 2, _TAIL_PROBABILITY)) - 1.0)
 
 
-def log_volume(poses: Array, dof: int) -> float:
+def log_volume(poses: Array, group: LieGroup) -> float:
     """Logarithm of the volume of poses within the extent of a trajectory (N, n, n), in metres and radians.
 
-    The extent is a box with the second moments of the positions; all rotations are possible, whose volume is
-    2 pi in the plane and 8 pi^2 in space, and where the scale is unknown (dof 7) all within a factor of two.
+    The extent is a box with the second moments of the positions; all rotations of the group are possible.
     """
     positions = poses[:, :-1, -1]
     variances = np.atleast_1d(np.linalg.eigvalsh(np.cov(positions.T)))
     # A uniform distribution over a length s has the variance s^2 / 12.
     sides = np.sqrt(12.0 * np.maximum(variances, _MIN_SIDE_VARIANCE * variances.max()))
-    rotations = 2.0 * np.pi if positions.shape[1] == 2 else 8.0 * np.pi**2
-    scales = 2.0 * np.log(_MAX_SCALE_RATIO) if dof == _SIMILARITY else 1.0
-    return float(np.log(np.maximum(sides, 1e-9)).sum() + np.log(rotations) + np.log(scales))
+    return float(np.log(np.maximum(sides, 1e-9)).sum() + np.log(group.volume_of_rotations))
 
 
 def not_significant(kept: Mask, false_positives: Array, rate: float = FALSE_DISCOVERY_RATE) -> Mask:
